@@ -245,6 +245,11 @@ def shifted(j: int, offset: float) -> Callable[[Arrays], Any]:
     return change
 
 
+def negated(j: int) -> Callable[[Arrays], Any]:
+    """Change of the sign of a joint in all signals."""
+    return scaled(**dict.fromkeys(("q", "qd", "tau"), of(j, -1.0)))
+
+
 CURRENTS = Layout(gain=None)
 UNIT = "q.unit qd.unit position.limits velocity.limits motion.unit columns.rate"
 DT = "time.scale"
@@ -264,7 +269,7 @@ ATTACKS = {
     "currents as torques": Fault("torque.current torque.unit", scaled(tau=[1 / x for x in GAINS])),
     "currents without gains": Fault("gains.unknown", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS),
     "currents, gains estimated": Fault(
-        "gains.lost", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS, model=Model(gains=True)
+        "", scaled(tau=[1 / x for x in GAINS]), layout=CURRENTS, model=Model(gains=True)
     ),
     "torques without gravity": Fault("torque.weightless", weightless),
     "sign of all torques": Fault("torque.sign", scaled(tau=-1.0)),
@@ -280,6 +285,9 @@ ATTACKS = {
     "a torque that leaps": Fault("torque.outliers", outlier),
     "1.5 s of motion": Fault("log.short rows.few", arm=Arm(seconds=1.5)),
     "three joints at rest": Fault("joint.unexcited", still),
+    "sign of joint 2 in all signals": Fault("motion.sign", negated(2)),
+    "sign of joint 5 in all signals": Fault("motion.sign", negated(5)),
+    "zero of joint 3 off by a quarter turn": Fault("joint.zero", shifted(3, math.pi / 2)),
     "zero of joint 2 off by 0.3 rad": Fault("joint.zero", shifted(2, 0.3), same=True),
     "torque constant of joint 3 off by 14 %": Fault("torque.factor", scaled(tau=of(3, 1 / 0.88)), same=True),
     "base tilted by 10 degrees": Fault("base.tilt", arm=Arm(tilt=math.radians(10)), same=True),
@@ -330,7 +338,7 @@ def told(name: str, fault: Fault, arm: str) -> Told:
         identified = identify(robot, smooth(log, rate=50.0), fault.model)
         found += identified.findings
         motion = smooth(read_log(test))
-        predicted = identified.by_these_gains().predict(motion)
+        predicted = identified.predict(motion)  # in N m, so errors of gains count
         tau = torch.from_numpy(motion.tau)
         error = float(((predicted.tau - tau).std(0) / tau.std(0)).mean())
         within = float(((tau >= predicted.low) & (tau <= predicted.high)).double().mean())

@@ -128,6 +128,22 @@ def test_a_threshold_is_not_passed_in_its_own_motion():
     torch.testing.assert_close(observer.threshold(log, 2.0), 2.0 * r.abs().amax(0))
 
 
+def test_a_threshold_does_not_see_rows_that_are_missing():
+    """Rows that were left out, in which the momentum changed, are no contact."""
+    q, qd, tau = (x[:, 0] for x in pushed(TWO, 1e-2))
+    signals = {"q": q, "qd": qd, "tau": torch.cat((tau, tau[-1:]))}
+    half, observer = len(q) // 2, MomentumObserver(TWO, GAIN, 1e-2)
+    kept = [*range(half - 3), *range(half, len(q))]
+    log = recorded(**{name: x.numpy() for name, x in signals.items()})
+    some = log._replace(time=log.time[kept], **{name: getattr(log, name)[kept] for name in signals})
+    parts = [
+        log._replace(time=log.time[part], **{name: getattr(log, name)[part] for name in signals})
+        for part in (slice(0, half - 3), slice(half, None))
+    ]
+    largest = torch.maximum(*(observer.threshold(part) for part in parts))
+    torch.testing.assert_close(observer.threshold(some), largest)
+
+
 def test_a_threshold_is_found_in_rows_of_a_given_rate():
     time = np.arange(0.0, 4.0, 1e-3)
     log = read_log({"time": time, **dict.fromkeys(("q", "qd", "tau"), np.sin(np.stack((time, 2 * time), 1)))}, rate=100)

@@ -7,11 +7,10 @@ from html import escape
 
 from torchdq.base.optional import imported
 from torchdq.command.trials import HEADER, Trial
-from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
 from torchdq.learning.identification.gains import RESTS
-from torchdq.learning.identification.identified import GAINS, PARAMETERS, Identified
+from torchdq.learning.identification.identified import FRICTION, GAINS, NUMBERED, PARAMETERS, STATED, Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import plot_torques
 
@@ -104,16 +103,13 @@ def _model(found: Identified) -> str:
     """Sections of what was chosen and found: friction, gains, and combinations of inertial parameters with errors."""
     parts = [] if found.selection is None else [f"<pre>{escape(str(found.selection))}</pre>"]
     if joints := found.parameter_rows()[1]:
-        parts.append(f"<p>Joints</p>{_table(PARAMETERS, joints)}")
+        parts.append(f"<p>Joints; {NUMBERED}</p>{_table(PARAMETERS, joints)}")
     if friction := found.friction_rows():
-        parts.append(f"<p>F{STATED[1:]}</p>{_table(COLUMNS, friction)}")
+        parts.append(f"<p>F{STATED[1:]}</p>{_table(FRICTION, friction)}")
     if found.gains is not None:
         parts.append(f"<p>Gains of the drives. {RESTS}</p>{_table(GAINS, found.gain_rows())}")
-    values = (found.base @ found.parameters).tolist()
-    base = zip(found.base_names, values, found.base_errors.tolist(), strict=True)
-    rows = [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in base]
-    combinations = _table(("combination", "estimate", "standard error"), rows)
-    parts.append(f"<details><summary>{len(rows)} combinations of parameters</summary>{combinations}</details>")
+    base = f"<pre>{escape(found.base_table)}</pre>"
+    parts.append(f"<details><summary>{found.rank} base parameters</summary>{base}</details>")
     return "\n".join(parts)
 
 
@@ -123,6 +119,6 @@ def _unidentifiable(found: Identified) -> str:
         return "<p>None: the samples identify every parameter.</p>"
     lines = "".join(f"<li>{escape(line)}</li>" for line in found.unidentifiable)
     return (
-        "<p>The samples do not identify these inertial parameters one by one, only the combinations above; they stay "
-        f"near the description. Torques do not depend on them.</p><ul>{lines}</ul>"
+        "<p>The samples do not identify these inertial parameters one by one, only the base parameters above; they "
+        f"stay near the description. Torques do not depend on them.</p><ul>{lines}</ul>"
     )

@@ -38,7 +38,7 @@ from torchdq.learning import (
 )
 from torchdq.learning.evaluate import MEANING, torques_by
 from torchdq.learning.identification.gains import RESTS
-from torchdq.learning.identification.identified import GAINS, UNITS
+from torchdq.learning.identification.identified import GAINS
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
@@ -287,20 +287,16 @@ def _outcome(
     text += [one.text(command_line=True) for one in found.findings if one.severity == "note"]
     text += filter(None, notes)
     rows = zip(found.names, found.parameters, found.errors, found.identifiable, strict=True)
-    slides, links = [not joint.turns for joint in found.robot.joint_types], len(found.robot.link_names)
-    of_each = [*UNITS * links, *(term.units[joint] for term in found.terms for joint in slides)]
-    units = [of_each[int((row == 1).int().argmax())] for row in found.base]  # of the parameter with a factor of one
-    base = zip(found.base_names, found.base @ found.parameters, found.base_errors, units, strict=True)
     data: dict[str, Any] = {
         "robot": found.robot.name,
         "verdict": measured.verdict.value,
         "summary": measured.summary,
-        "evaluation": {name: x for name, x in measured._asdict().items() if name != "findings"},
+        "evaluation": {name: x for name, x in measured._asdict().items() if name not in ("findings", "far")},
         "findings": [one._asdict() for one in (*found.findings, *measured.findings)],
         "model": None if selection is None else selection.chosen.name,
         "parameters": [{"name": name, "estimate": x, "error": e, "identifiable": known} for name, x, e, known in rows],
         "base_parameters": [
-            {"combination": name, "estimate": x, "error": error, "unit": unit} for name, x, error, unit in base
+            dict(zip(("combination", "estimate", "error", "unit"), row, strict=True)) for row in found.base_rows()
         ],
         "unidentifiable": unidentifiable,
         "noise": found.noise,

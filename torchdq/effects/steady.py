@@ -21,8 +21,10 @@ CREEP, NARROW = 1e-30, 1e-40  # speed just above rest, and the sign width there 
 DECIMALS = 9  # smaller friction torques are rounding errors or those of creeping
 
 
-def at_speeds(effects: Sequence[Effect], n: int) -> tuple[tuple[str, ...], ...]:
-    """Friction torques [N m or N] of resolved effects, a row for each of `SPEEDS` with a text for each joint.
+def at_speeds(
+    effects: Sequence[Effect], n: int, speeds: Sequence[float | Sequence[float]] = SPEEDS
+) -> tuple[tuple[str, ...], ...]:
+    """Friction torques [N m or N] of resolved effects, a row for each speed, of all joints or of each, a text a joint.
 
     "0.5" holds in both directions, "0.5/0.7" forwards and backwards, "0.5 + 0.1 load" depends on the load. It is the
     torque in steady motion at the temperature of the coefficients. At rest, signs that are smooth below `SHARP` are
@@ -37,8 +39,9 @@ def at_speeds(effects: Sequence[Effect], n: int) -> tuple[tuple[str, ...], ...]:
     if not friction or not all(map(_known, friction)):
         return ()
     found = []
-    for speed in SPEEDS:
-        ways = [_torques(friction, speed or CREEP, way, n) for way in (1.0, -1.0)]
+    for speed in speeds:
+        each = [x or CREEP for x in (speed if isinstance(speed, Sequence) else [speed] * n)]
+        ways = [_torques(friction, each, way, n) for way in (1.0, -1.0)]
         found.append(tuple("/".join(dict.fromkeys(both)) for both in zip(*ways, strict=True)))
     return tuple(found)
 
@@ -56,18 +59,18 @@ def _known(effect: Effect) -> bool:
     return all(is_number(x) or (isinstance(x, tuple) and all(map(is_number, x))) for x in values)
 
 
-def _torques(effects: Sequence[Friction], speed: float, way: float, n: int) -> list[str]:
-    """Friction of each joint at a speed in one direction."""
-    q, qd, inputs = (0.0,) * n, (way * speed,) * n, {TEMPERATURE: (0.0,) * n}
+def _torques(effects: Sequence[Friction], speeds: Sequence[float], way: float, n: int) -> list[str]:
+    """Friction of each joint at its speed in one direction."""
+    q, qd, inputs = (0.0,) * n, tuple(way * speed for speed in speeds), {TEMPERATURE: (0.0,) * n}
     found = []
     for effect in effects:
-        if speed == CREEP and getattr(effect, "sign_width", SHARP) < SHARP:
+        if max(speeds) == CREEP and getattr(effect, "sign_width", SHARP) < SHARP:
             effect = replace(effect, sign_width=NARROW)  # type: ignore[call-arg]
         found.append(effect.impedances_at_end(q, qd, inputs, _settled(effect, q, qd), 0.0))
     result = []
     for i in range(n):
         D, f, g = total([row[i] for row in found])
-        size, share = round(way * (D * qd[i] + f), DECIMALS), round(g * speed, DECIMALS)
+        size, share = round(way * (D * qd[i] + f), DECIMALS), round(g * speeds[i], DECIMALS)
         words = ([f"{size:.4g}"] if size or not share else []) + ([f"{share:.4g} load"] if share else [])
         result.append(" + ".join(words))
     return result

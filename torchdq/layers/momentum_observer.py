@@ -29,6 +29,7 @@ from torchdq.robot.argument import require_motors, require_robot
 from torchdq.robot.robot import constants
 
 FUNCTION = "joint_momentum"
+GAP = 1.5  # times the median step from which rows are missing
 
 
 class ObserverState(NamedTuple):
@@ -157,7 +158,8 @@ class MomentumObserver(nn.Module):
         """Torques [n] that |r| does not reach in a motion without contacts, with a margin for others.
 
         Args:
-            motion: what `torchdq.learning.read_log` or `smooth` returns; as fast as the motions to be watched.
+            motion: what `torchdq.learning.read_log` returns, as fast as the motions to be watched, with rests if those
+                rest. Motions of `smooth` have none: the estimate starts again from zero after each gap.
             margin: factor of the largest |r| in it.
         """
         require_number("margin", margin, positive=True)
@@ -170,8 +172,12 @@ class MomentumObserver(nn.Module):
         require_motors(self.model.robot, layout.coupling)
         if not np.all(layout.known_gains):
             raise ArgumentError("motion must have torques, found efforts of unknown gains; give Layout(gain=...)")
-        time, q, qd, tau = map(torch.as_tensor, signals.values())
-        return margin * self.series(q, qd, 0.5 * (tau[1:] + tau[:-1]), time.diff()).abs().amax(0)
+        rows = [torch.as_tensor(x) for x in signals.values()]
+        step = rows[0].diff()
+        gaps = (torch.nonzero(step > GAP * step.median())[:, 0] + 1).tolist()
+        parts = zip(*(torch.tensor_split(x, gaps) for x in rows), strict=True)
+        r = [self.series(q, qd, 0.5 * (tau[1:] + tau[:-1]), t.diff()) for t, q, qd, tau in parts if len(t) > 1]
+        return margin * torch.cat(r).abs().amax(0)
 
     def force(
         self,

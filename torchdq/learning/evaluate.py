@@ -58,6 +58,7 @@ class Evaluation(NamedTuple):
     file: Tensor | None = None  # [n] error of a file of the robot found; None: there is no file
     findings: tuple[Finding, ...] = ()  # what is probably wrong in the motions
     forecast: Tensor | None = None  # [n] error of what was identified on parts left out; None: none were
+    far: tuple[Finding, ...] = ()  # links whose masses are far from the description, with their factors
 
     @property
     def verdict(self) -> Verdict:
@@ -84,10 +85,13 @@ class Evaluation(NamedTuple):
             both = f"{self._verdict(self.found).value}, {whole:.1%}"
             text += f" The identified model: {both}; a file cannot represent all of it."
         if self.forecast is not None and whole > UNLIKE * float(self.forecast.mean()):
-            unlike = "these motions are unlike those that were learned from, or rest where those moved"
+            unlike = "these motions, or their pauses, are unlike those that it was identified from"
             text += f" The forecast was {float(self.forecast.mean()):.1%}: {unlike}."
         if self.verdict is Verdict.KEEP_DESCRIPTION:
             return text
+        if self.far:
+            masses = ", ".join(f"{one.subject} ({one.value:.2g} times)" for one in self.far)
+            text += f" But its masses are far from those described, {masses}: is it this robot, with torques in N m?"
         worst = int(used.argmax())
         if float(used[worst]) > FAIR:
             own = float(self.found[worst])
@@ -158,7 +162,8 @@ def evaluate(
     within = ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0)
     chosen = found.selection
     forecast = chosen.chosen.scores.mean(0).sqrt() if chosen is not None else None
-    return Evaluation(described.joint_names, seconds, before, after, within, of_file, findings, forecast)
+    far = tuple(one for one in found.findings if one.code == "mass.far")
+    return Evaluation(described.joint_names, seconds, before, after, within, of_file, findings, forecast, far)
 
 
 def torques_by(found: Identified, motions: Motion | Sequence[Motion]) -> Sequence[Motion]:

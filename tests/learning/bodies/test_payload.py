@@ -163,6 +163,28 @@ def test_torques_of_a_payload_are_explained(arm, empty):
         assert identify_payload(empty, *held(arm)).findings == ()
 
 
+def held_by_friction(arm, moved):
+    """Torques with a payload, of rows whose every third is at rest, held by dry friction of any size up to its own."""
+    q, qd, qdd = moved
+    qd[::3] = qdd[::3] = 0
+    tau = with_friction(arm.with_payload(MASS, COM), q, qd, qdd, seed=7)
+    tau[::3] += 10 * torch.rand(*tau[::3].shape, generator=torch.Generator().manual_seed(0)).double() - 5
+    return q, qd, qdd, tau
+
+
+def test_dry_friction_at_stops_is_explained(arm, empty):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert identify_payload(empty, *held_by_friction(arm, moving(400, seed=7))).findings == ()
+
+
+def test_poses_approached_from_one_side_have_dry_friction_of_unknown_size(arm, empty):
+    at_rest = [x[::3] for x in held_by_friction(arm, moving(60, seed=7))]
+    with warned(LogWarning):
+        findings = identify_payload(empty, *at_rest).findings
+    assert {one.code for one in findings} == {"payload.unexplained"}
+
+
 @pytest.mark.parametrize(
     ("wrong", "joints"),
     [

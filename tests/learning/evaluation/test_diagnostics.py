@@ -123,7 +123,7 @@ def test_columns_in_another_order_have_a_finding(name):
 
     def code_and_signals(wrong):
         (one,) = found(robot, wrong)
-        return one.code, one.expected.removeprefix("the ").partition(" must be")[0], one.subject
+        return one.code, one.expected.removeprefix("the ").partition(" should be")[0], one.subject
 
     everyone, (a, b) = ", ".join(robot.joint_names), (robot.joint_names * 2)[1:3]
     assert code_and_signals(data._replace(tau=data.tau.flip(1))) == ("columns.reversed", "torques", everyone)

@@ -1,4 +1,4 @@
-"""A joint's zero, a drive's constant and a tilted base are named with their size, and nothing where there are none."""
+"""A joint's zero or sign, a drive's constant and a tilted base are named, and nothing where there are none."""
 
 import math
 
@@ -19,6 +19,8 @@ def faulty(kind, j=0, size=0.0):
     unit = torch.eye(robot.n).double()[j]
     if kind == "joint.zero":
         return robot, data._replace(q=data.q + size * unit)
+    if kind == "motion.sign":  # of a joint, in all signals
+        return robot, type(data)(*(x * (1 - 2 * unit) for x in data))
     if kind == "torque.factor":
         return robot, data._replace(tau=data.tau * (1 + (size - 1) * unit))
     if kind == "payload.changed":
@@ -34,8 +36,11 @@ def faulty(kind, j=0, size=0.0):
     return robot, data
 
 
+OF_JOINTS = ("joint.zero", "torque.factor", "motion.sign")
 FAULTS = [
     ("joint.zero", 3, -0.2),
+    ("motion.sign", 4, None),
+    ("joint.zero", 2, -math.pi / 2),
     ("torque.factor", 2, 0.7),
     ("base.tilt", 0, math.radians(40)),
     ("payload.changed", 0, 5.0),
@@ -47,8 +52,15 @@ FAULTS = [
 def test_faults_are_named_with_their_size(kind, j, size):
     robot, data = faulty(kind, j, size)
     found, (one,) = with_findings(fitted, robot, *data)
-    assert one.code == kind and one.subject == (JOINTS[j] if kind in ("joint.zero", "torque.factor") else "")
-    assert one.value == pytest.approx(size, rel=0.05) and one in found.findings
+    assert one.code == kind and one.subject == (JOINTS[j] if kind in OF_JOINTS else "")
+    assert one.value == (size and pytest.approx(size, rel=0.05)) and one in found.findings
+
+
+def test_faults_that_explain_as_much_are_named_too():
+    """A wrist that turns the other way is one whose joint before it has turned round."""
+    robot, data = faulty("motion.sign", 4)
+    _, (one,) = with_findings(fitted, robot, *data)
+    assert one.subject == JOINTS[4] and f"or at {JOINTS[3]} with" in one.found
 
 
 def test_there_are_none_of_an_arm_that_is_only_heavier():

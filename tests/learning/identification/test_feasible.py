@@ -50,3 +50,15 @@ def test_a_minimum_is_found_in_few_evaluations_where_slopes_are_rounded():
         assert settled and near.evaluations < 50
         slope = Distance.slopes(near, y)[0] + V @ (2 * e * (y @ V - w))
         assert float(slope.abs().max()) < 1e-4
+
+
+def test_a_start_that_cannot_exist_is_none():
+    """As one of a body at the edge of what can exist, which rounding takes beyond it."""
+    generator = torch.Generator().manual_seed(0)
+    e, w = 10.0 ** torch.arange(10).double(), 0.1 * torch.randn(10, generator=generator).double()
+    V = torch.linalg.qr(torch.randn(10, 10, generator=generator).double()).Q
+    near, facts = Distance(1, torch.zeros(0, dtype=torch.bool), torch.zeros(0).double()), Information(e, V, w, e[:1])
+    start = -10 * torch.ones(10, dtype=torch.float64)
+    assert near.distance(start).isinf()
+    (found, settled), (plain, _) = minimum(near, facts, 1.0, start), minimum(near, facts, 1.0)
+    assert settled and torch.equal(found, plain)

@@ -14,10 +14,11 @@ from scipy.optimize import nnls
 import torchdq
 from torchdq import Scene, effects
 from torchdq.base.tables import table
-from torchdq.dynamics.friction import COLUMNS
+from torchdq.findings import Finding
 from torchdq.learning import Evaluation, Model, Samples, Verdict, evaluate, identify
 from torchdq.learning.evaluate import FAIR
 from torchdq.learning.identification.friction_selection import _nonnegative
+from torchdq.learning.identification.identified import FRICTION
 
 DESCRIBED = torchdq.Robot.from_urdf(PAIR)
 MOVED = [x[0] for x in states(1, 600, seed=9)]
@@ -92,9 +93,20 @@ def test_the_friction_at_named_speeds_is_right_where_its_parts_are_not():
     found = identify(DESCRIBED, Samples(q, qd, qdd, tau + 0.005 * random(*tau.shape)))
     rows = found.friction_rows()
     assert [row[0] for row in rows] == ["one", "two"] and found.coulomb.max() < 0.3
-    stated = double(*[[float(x) for x in row[2:]] for row in rows])
-    torch.testing.assert_close(stated, real(double(0.1, 1.0)).expand(2, 2), rtol=0.05, atol=0)
-    assert table(COLUMNS, rows) in str(found)
+    stated = double(*[[float(x) for x in row[2:4]] for row in rows])
+    speeds = torch.stack([torch.full((2,), 0.1), qd.abs().amax((0, 1))], 1)
+    torch.testing.assert_close(stated, real(speeds.double()), rtol=0.05, atol=0)
+    assert [float(row[4]) for row in rows] == pytest.approx(speeds[:, 1].tolist(), rel=5e-3)
+    assert table(FRICTION, rows) in str(found)
+
+
+def test_base_parameters_are_tabled_with_all_their_terms():
+    q, qd, qdd = states(2, 200)
+    found = fitted(DESCRIBED, q, qd, qdd, torchdq.inverse_dynamics(DESCRIBED, q, qd, qdd), friction=None)
+    for row, (name, value, error, unit) in zip(found.base, found.base_rows(), strict=True):
+        assert len(name.split(" + ")) + name.count(" - ") == int((row != 0).sum())
+        assert value == pytest.approx(float(row @ found.parameters)) and error > 0
+        assert unit == found.units[found.names.index(" ".join(name.split()[:2]))] and f"{value:.4g}" in found.base_table
 
 
 def test_no_friction_of_a_file_is_negative():
@@ -117,6 +129,8 @@ def test_a_verdict_is_not_good_where_one_joint_of_the_file_is_far_off():
     one = of(0.02, 0.02, 0.02, 0.02, FAIR + 0.1)
     assert one.verdict is Verdict.FAIR and "Worst is e with 40.0%, 2.0% with all that was found." in one.summary
     assert of(*[0.9] * 5).verdict is Verdict.KEEP_DESCRIPTION and of(found=0.5).verdict is Verdict.POOR
+    far = (Finding("mass.far", "link2", value=0.26), Finding("mass.far", "link3", value=5.0))
+    assert "far from those described, link2 (0.26 times), link3 (5 times):" in of()._replace(far=far).summary
     for kind, some in ((Verdict.GOOD, of()), (Verdict.KEEP_DESCRIPTION, of(*[0.9] * 5))):
         assert some.summary.startswith(f"{kind.value}: in 5.0 s") and str(some).endswith(some.summary)
 

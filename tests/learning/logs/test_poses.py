@@ -15,6 +15,23 @@ REAL = ARM.replace(mass=1.1 * ARM.mass)
 DRY = torch.tensor([8.0, 10.0, 6.0, 3.0, 2.0, 2.0], dtype=torch.float64)
 
 
+def slow(arm, rest):
+    """Log without noise that rests at 20 poses between quintic motions, with friction of the motion before."""
+    g, side, dt = np.random.default_rng(0), -1.0, 0.01
+    poses = g.uniform(-2, 2, (20, 1, 6)) + np.array([[-0.1], [0.0], [0.1], [0.0]])
+    rows, hold, last = [], np.ones((round(rest / dt), 1)), poses[0, 0] + 0.1
+    for stop in poses.reshape(-1, 6):
+        t = np.arange(0, 1, dt / max(0.4, abs(stop - last).max() / 0.5))[:, None]
+        side = np.where(stop == last, side, np.sign(stop - last))
+        way, rate = t**3 * (10 - 15 * t + 6 * t**2), 30 * t**2 * (1 - t) ** 2
+        rows += [(last + way * (stop - last), np.where(rate > 0, side, rows[-1][1][-1] if rows else side))]
+        rows += [(stop * hold, side * hold)]
+        last = stop
+    q, side = (np.concatenate(x) for x in zip(*rows, strict=True))
+    tau = torchdq.inverse_dynamics(arm, *(torch.from_numpy(x) for x in (q, 0 * q, 0 * q))).numpy() + DRY.numpy() * side
+    return read_log({"time": dt * np.arange(len(q)), "q": q, "qd": None, "tau": tau})
+
+
 def log(arm, seed=0, sides=(1, -1), speed=True):
     """Log that rests at 25 poses, each after a step from these sides, with friction that differs from row to row."""
     g = np.random.default_rng(seed)
@@ -41,6 +58,21 @@ def test_friction_cancels_in_poses_approached_from_both_sides(speed):
     gravity = torchdq.inverse_dynamics(REAL, *poses.samples[:3])
     assert float((poses.tau - gravity).abs().max()) < 0.05
     assert torch.allclose(poses.friction, 0.95 * DRY.expand_as(poses.friction), rtol=0.03)
+
+
+@pytest.mark.parametrize("rest", [1.1, 4.0])
+def test_the_slow_begin_of_the_next_motion_is_no_rest(rest):
+    poses = slow(REAL, rest).static_poses()
+    gravity = torchdq.inverse_dynamics(REAL, *poses.samples[:3])
+    assert len(poses.q) == 20
+    assert float((poses.tau - gravity).abs().max()) < 1e-12 * float(gravity.abs().max())
+    assert torch.allclose(poses.friction, DRY.expand_as(poses.friction), rtol=1e-11)
+
+
+def test_rests_that_are_too_short_are_said_to_be():
+    with refused(LogError):
+        slow(REAL, 0.8).static_poses()
+    assert len(slow(REAL, 0.8).static_poses(seconds=0.7).q) == 20
 
 
 def test_a_tool_is_weighed_at_rest():

@@ -55,6 +55,16 @@ def test_names_with_blanks_dashes_units_and_quotation_marks_are_found(tmp_path):
     assert_holds(read_log(path, Layout(columns=names | {"q": "arm_{1}_position"})), atol=1e-7)
 
 
+def test_lines_above_the_names_and_units_below_them_are_left_out(tmp_path):
+    path = tmp_path / "log.csv"
+    above = "Trace V3.2\nRate;100\n\n", "# arm; free\n# 2 joints\n", ""
+    for lines, units in zip(above, (";".join(["ms", *["°"] * 6]) + "\n", "", ""), strict=True):
+        np.savetxt(path, TABLE, fmt="%.12f", delimiter=";", header=lines + ";".join(HEADS), comments="")
+        head, rows = lines + ";".join(HEADS) + "\n", path.read_text().partition(HEADS[-1] + "\n")[2]
+        path.write_bytes((head + units + rows.replace(".", ",")).encode("cp1252"))
+        assert_holds(read_log(path))
+
+
 def test_decimal_commas_beside_semicolons_are_points(tmp_path):
     path = tmp_path / "log.csv"
     np.savetxt(path, TABLE, fmt="%.12f", delimiter=";", header=";".join(HEADS), comments="")

@@ -27,6 +27,7 @@ from torchdq.learning.evaluation.statistics import correlation_times
 from torchdq.learning.identification.base_parameters import base_names, base_of, inverse_of
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.solution import nearest, of_numbers
+from torchdq.learning.identification.terms import at_rest
 from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
@@ -34,6 +35,7 @@ from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, moved, pseudo_inertia, relative
 
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
+MOVING = 0.1  # least part of the rows in which a joint must slide to be judged by these alone
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
 NAMES = ("mass", *(f"com {x}" for x in "xyz"), *(f"inertia {x}" for x in ("xx", "xy", "yy", "xz", "yz", "zz")))
@@ -157,8 +159,9 @@ def identify_payload(
         model = Y @ empty.by_these_gains().spread[: Y.shape[-1]]
         pi, covariance = _estimate(body, changes, residual, weight, mass.sqrt() * C, prior, model)
         both = torch.cat([body, changes], -1)
-        rms, before = (_solved(Z, residual, weight)[2].square().mean(0).sqrt() for Z in (both, changes))
-        findings = _unexplained(empty, (q, qd, qdd, tau), rms, torch.hypot(variance.sqrt(), empty.model))
+        left, without = (_solved(Z, residual, weight)[2] for Z in (both, changes))
+        rms, before = (x.square().mean(0).sqrt() for x in (left, without))
+        findings = _unexplained(empty, (q, qd, qdd, tau), left, torch.hypot(variance.sqrt(), empty.model))
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
     quantities, errors = _quantities(pi), (slopes @ covariance @ slopes.T).diagonal().sqrt()
     found, own_errors = ((x[0], x[1:4], x[4:]) for x in (quantities, errors))
@@ -181,18 +184,27 @@ def _unidentifiable(robot: Robot, frame: str, body: Tensor) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(INERTIAL) if k not in single)
 
 
-def _unexplained(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tensor) -> tuple[Finding, ...]:
-    """Joints whose residual torques [n] are far larger than those of the empty arm; warns of them and of the cause."""
+def _unexplained(empty: Identified, rows: Sequence[Tensor], left: Tensor, usual: Tensor) -> tuple[Finding, ...]:
+    """Joints whose residuals [rows, n] are far larger than those of the empty arm [n]; warns of them and of the cause.
+
+    Rows at rest, where dry friction may be anything, count only at joints that hardly move.
+    """
+    moving = 1 - at_rest(rows[1], empty.sign_width)
+    still = moving.mean(0) < MOVING
+    weight = torch.where(still, torch.ones_like(moving), moving)
+    rms = ((weight * left.square()).sum(0) / weight.sum(0)).sqrt()
     far = (rms > WORSE * usual) & (rms > MATTERS * rows[-1].square().mean(0).sqrt())
-    claim = "residual torques must be like those of the empty arm"
+    claim = "residual torques should be like those of the empty arm"
     cure = "is a sign, gain or column another than then, or the body elsewhere?"
     finding = Finding("payload.unexplained", "", claim, "{:.1f} times as large", cure)
-    findings = tuple(of_joints(empty.robot.joint_names, far, finding, rms / usual))
+    names, ratio = empty.robot.joint_names, rms / usual
+    held = finding._replace(cure="dry friction at rest may be anything: approach each pose from both sides")
+    findings = (*of_joints(names, far & ~still, finding, ratio), *of_joints(names, far & still, held, ratio))
     if findings:
         robot = empty.robot.to(DTYPE, "cpu")
         joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)
         found = f"no payload explains the torques: residuals are larger than those of the empty arm at {joints}"
-        cause = merged(diagnose(robot, partial(inverse_dynamics, robot), rows, empty.sign_width)) or cure
+        cause = merged(diagnose(robot, partial(inverse_dynamics, robot), rows, empty.sign_width)) or findings[0].cure
         warnings.warn(LogWarning(f"{found}; the payload may be wrong beyond its errors: {cause}"), stacklevel=4)
     return findings
 

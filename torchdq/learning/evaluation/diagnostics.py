@@ -1,12 +1,13 @@
 """Diagnostics of measurements against a robot's description: wrong units, signs and orders of columns, by joint.
 
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
-an offset are allowed for. Where it does not, the measurements are tried with usual faults of logs undone: a sign, two
-joints exchanged, all joints reversed or sorted by name, in some of the signals. The fault that explains them far better
-is reported. Other faults are checked first: outliers, motions beyond the limits of the description, constant torques,
-wrong units, currents without a gain, and torques from which the drives have removed gravity.
+an offset are allowed for. Where it does not, the measurements are tried with usual faults of logs undone: a sign, a
+zero, two joints exchanged, all joints reversed or sorted by name, in some of the signals. The fault that explains them
+far better is reported. Other faults are checked first: outliers, motions beyond the limits of the description, constant
+torques, wrong units, currents without a gain, and torques from which the drives have removed gravity.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, compress, product
@@ -45,6 +46,7 @@ class Thresholds:
     unexplained: float = 0.08  # part of a joint's torque left unexplained, from which other readings are tried
     gain: float = 0.15  # least sum of these parts that another reading must explain
     better: float = 3.0  # times less that it must leave unexplained
+    equal: float = 0.7  # part of what it leaves from which another one explains as much
     still: float = 1e-6  # change of a torque, relative to its size, that is none
     moving: float = 0.1  # least part of the rows in which a joint must move to be judged by a fit
     faint: float = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
@@ -59,6 +61,7 @@ class Thresholds:
 AT = Thresholds()
 WIDTHS = (0.1, 1.0, 3.0, 10.0, 30.0)  # widths of dry friction that are tried, in multiples of the one assumed
 WIDE = 12  # most joints of which every pair is tried; of more, neighbours alone
+QUARTERS = (math.pi / 2, -math.pi / 2, math.pi)  # of a turn, that a zero is often off by
 SIGNALS = ("q", "qd", "qdd", "tau")
 GROUPS = {  # signals that a reading changes
     "torques": ("tau",),
@@ -114,7 +117,7 @@ def unexplained(
     part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
     driven = (size > AT.faint * size.max()) & (size > AT.driven * described.var(0))
     poor = _moves(qd, sign_width) & driven & (part > AT.poor)
-    claim = "the fit must explain most of the torque's variance"
+    claim = "the fit should explain most of the torque's variance"
     cure = "are units, signs, order of joints and the robot itself as described, and torques measured at the joints?"
     return of_joints(names, poor, Finding("torque.unexplained", "", claim, "{:.0%}", cure), (1 - part).clamp_min(0))
 
@@ -126,7 +129,7 @@ def uneven(names: Sequence[str], residual: Tensor, tau: Tensor) -> list[Finding]
     sizes = torch.stack([part.square().mean(0).sqrt() for part in residual.chunk(4)])
     ratio = sizes.amax(0) / sizes.sort(0).values[-2].clamp_min(1e-30)
     far = (ratio > AT.uneven) & (sizes.amax(0) > AT.matters * tau.std(0))
-    claim = "residuals must be alike throughout"
+    claim = "residuals should be alike throughout"
     cure = "did something change there: the load, a contact, a sensor? look at its picture, and leave these rows out"
     finding = Finding("residual.uneven", "", claim, "{:.2g} times the others in quarter {:.0f} of the rows", cure)
     return of_joints(names, far, finding, ratio, sizes.argmax(0) + 1)
@@ -154,7 +157,7 @@ def misshapen(
     before, after = (_rest(tau - fitted.cpu(), columns) for columns in (known, known + shapes))
     explained = (before.square() - after.square()).clamp_min(0).sqrt()
     other = _moves(qd, sign_width) & (after < AT.shaped * before) & (explained > AT.seen * tau.std(0))
-    claim = "the shape of its dry friction must be the one fitted, or it biases dry and viscous friction"
+    claim = "the shape of its dry friction should be the one fitted; another biases dry and viscous friction"
     fault = Finding("friction.shape", "", claim, "a residual of {1:.2g}, {2:.2g} with another shape", cure, option)
     return of_joints(names, other, fault, explained, before, after)
 
@@ -186,7 +189,7 @@ def _constant(described: Tensor, names: Sequence[str], rows: Sequence[Tensor], s
     still = tau.amax(0) - tau.amin(0) <= AT.still * tau.abs().amax(0)
     dead = still & _moves(qd, sign_width) & (varies > AT.faint * varies.max())
     cure = "is the sensor connected, and is it the right column? leave the log out, or measure again"
-    claim = "the measured torque must change with the motion, as the described one does"
+    claim = "the measured torque should change with the motion, as the described one does"
     return of_joints(names, dead, Finding("torque.constant", "", claim, "{:.3g} in all rows", cure), tau[0])
 
 
@@ -204,7 +207,15 @@ def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float, lef
     if not 2 * int(shown.sum()) > int(loaded.sum()):
         return []
     cure = "add torchdq.inverse_dynamics(robot, q) to them"
-    return [Finding("torque.weightless", "tau", "torques must include gravity", "torques explained without", cure)]
+    return [
+        Finding(
+            "torque.weightless",
+            "tau",
+            "torques should include gravity",
+            "torques without it",
+            cure,
+        )
+    ]
 
 
 def _compared(described: Tensor, rows: Sequence[Tensor], sign_width: float) -> _Explained:
@@ -234,13 +245,13 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
     common = len(sure) >= AT.several and bool(sure.min() >= AT.common) and bool(sure.max() <= AT.spread * sure.min())
     large = (factor >= AT.shared) & (sure >= AT.unit).any() | (fit.trusted & common)
     if bool((small | large).any()):
-        claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
+        claim = "the unit of tau should be N m (N for a joint that slides), measured at the joint"
         cure, option = (f"is the unit right? {way} multiplies tau" for way in ("Layout(gain=...)", "--gains"))
         return of_joints(names, small | large, Finding("torque.unit", "", claim, TIMES, cure, option), factor)
     small = fit.trusted & (factor * AT.current <= 1)
     if not 2 * int(small.sum()) > int(fit.trusted.sum()):
         return []
-    claim = "tau must be a torque, not a current of a drive whose gain is missing"
+    claim = "tau should be a torque, not a current of a drive whose gain is missing"
     cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and Model(gains=True) to identify"
     option = "give --gains, torque per ampere at the joints, or --estimate-gains"
     return of_joints(names, small, Finding("torque.current", "", claim, TIMES, cure, option), factor)
@@ -248,13 +259,21 @@ def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
 
 def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
     """Finding about another reading of the measurements that explains them far better."""
-    bad, best, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[Finding]()
+    bad, most, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[tuple[float, Finding]]()
     for finding, reading in _readings(torques, robot, rows, sign_width, left):
         parts = _left(torques, reading, sign_width, left)
         tried = float(parts.sum())
-        if tried < best and AT.better * float(parts[bad].sum()) < float(left[bad].sum()):
-            best, found = 0.9 * tried, [finding]  # the first of equals
-    return found
+        if tried < most and AT.better * float(parts[bad].sum()) < float(left[bad].sum()):
+            found.append((tried, finding))
+    return first_of_equals(found, "a far better fit")
+
+
+def first_of_equals(found: Sequence[tuple[float, Finding]], better: str) -> list[Finding]:
+    """First finding of those that leave least unexplained, or nearly; it names a sign or zero among the others."""
+    equals = [one for left, one in found if AT.equal * left <= min(left for left, _ in found)]
+    others = {one.code: one for one in reversed(equals) if one.code in ("joint.zero", "motion.sign")}
+    also = [f"or at {one.subject} {one.found}" for one in others.values() if one.code != equals[0].code]
+    return [one._replace(found=f"{better} {', '.join([one.found, *also])}") for one in equals[:1]]
 
 
 def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> Tensor:
@@ -279,7 +298,7 @@ def _readings(
     flipped = (left - _left(torques, [*rows[:3], -rows[3]], sign_width, left) > AT.gain / 2).to(device)
     if bool(flipped.any()):
         of = ", ".join(compress(names, flipped))
-        yield _sign("torques", of), read(("tau",), torch.where(flipped, -plain, plain))
+        yield sign_finding("torques", of), read(("tau",), torch.where(flipped, -plain, plain))
     by_name = torch.tensor(sorted(same.tolist(), key=lambda j: names[j]), device=device).argsort()
     orders = [
         ("columns.reversed", ", ".join(names), "with all joints in reverse", same.flip(0)),
@@ -292,21 +311,34 @@ def _readings(
             orders.append(("columns.swapped", f"{names[i]}, {names[j]}", "with both exchanged", order))
     for group, signals in GROUPS.items():
         for code, subject, other, order in orders:
-            claim = f"the {group} must be in the order of the robot's joints"
-            fault = Finding(code, subject, claim, f"a far better fit {other}", "reorder the columns")
+            claim = f"the {group} should be in the order of the robot's joints"
+            fault = Finding(code, subject, claim, other, "reorder the columns")
             yield fault, read(signals, plain, order)
         if signals != ("tau",):
             for j, name in compress(enumerate(names), bad):
-                yield _sign(group, name), read(signals, torch.where(same == j, -plain, plain))
+                yield sign_finding(group, name), read(signals, torch.where(same == j, -plain, plain))
         for turn, (_, unit, other, times, factor) in () if "tau" in signals else UNITS.items():
-            joints, claim = turns == turn, f"the {group} must be in {unit}"
-            found, (way, option) = f"a far better fit in {other}", scales(signals, turn)
+            joints, claim = turns == turn, f"the {group} should be in {unit}"
+            found, (way, option) = f"in {other}", scales(signals, turn)
             cure, subject = f"multiply them by {times}, as {way} does", ", ".join(compress(names, joints))
             fault = Finding("motion.unit", subject, claim, found, cure, f"{option} reads them", value=factor)
             yield fault, read(signals, torch.where(joints, factor * plain, plain))
+    for j, off in product(compress(range(n), torch.tensor(bad) & turns.cpu()), QUARTERS):
+        q = rows[0] - off * (same == j)
+        yield zero_finding(names[j], off, True), [q, *rows[1:]]
 
 
-def _sign(group: str, of: str) -> Finding:
-    claim = f"the {group} must have the signs of the description"
+def zero_finding(of: str, off: float, turns: bool) -> Finding:
+    """Finding about the zero of a joint that turns, or slides."""
+    off = math.remainder(off, 2 * math.pi) if turns else off
+    found = f"with {off:.3g} {'rad' if turns else 'm'} taken from q"
+    cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
+    claim = "the zero of q should be that of the description"
+    return Finding("joint.zero", of, claim, found, cure, option, value=off)
+
+
+def sign_finding(group: str, of: str) -> Finding:
+    """Finding about joints whose signals of a group have the wrong sign."""
+    claim = f"the {group} should have the signs of the description"
     code = "torque.sign" if group == "torques" else "motion.sign"
-    return Finding(code, of, claim, "a far better fit with the opposite", "reverse them in the log")
+    return Finding(code, of, claim, "with opposite signs", "negate them in the log")

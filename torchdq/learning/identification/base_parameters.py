@@ -44,18 +44,18 @@ def inverse_of(size: Tensor) -> Tensor:
     return torch.where(size > 0, 1 / size, 0.0)
 
 
-def base_names(base: Tensor, names: Sequence[str], sizes: Tensor) -> tuple[str, ...]:
+def base_names(base: Tensor, names: Sequence[str], sizes: Tensor, most: int | None = 3) -> tuple[str, ...]:
     """Names of combinations base [rank, k] of parameters with names [k]: `link2 Izz + 0.0825 link3 mx`.
 
-    The parameter whose factor is one leads; of the others, the two of the largest factor times `sizes` [k] are named.
+    The parameter whose factor is one leads; the others follow by their factor times `sizes` [k], up to `most` terms.
     """
     found = []
     for row in base:
         lead = int((row == 1).nonzero()[0]) if bool((row == 1).any()) else int(row.abs().argmax())
         others = [i for i in row.nonzero()[:, 0].tolist() if i != lead]
         terms = [names[lead]]
-        for i in sorted(others, key=lambda i: -abs(float(row[i] * sizes[i])))[:2]:
+        for i in sorted(others, key=lambda i: -abs(float(row[i] * sizes[i])))[: most and most - 1]:
             size = f"{abs(float(row[i])):.3g} " if abs(abs(float(row[i])) - 1) > 1e-6 else ""
             terms.append(f"{'-' if row[i] < 0 else '+'} {size}{names[i]}")
-        found.append(" ".join(terms) + (" ..." if len(others) > 2 else ""))
+        found.append(" ".join(terms) + (" ..." if len(others) >= len(terms) else ""))
     return tuple(found)

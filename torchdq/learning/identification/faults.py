@@ -2,12 +2,13 @@
 
 A fit that lacks such a fault biases masses and friction. So the search starts from the description: each fault adds one
 or two unknowns x to the model tau = Z(x) phi, which Gauss-Newton estimates together with phi and constant torques. The
-fault that explains most of the squared residual is reported.
+fault that explains most of the squared residual is reported, with others that explain as much.
 """
 
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -16,6 +17,7 @@ from torch import Tensor
 from torchdq.findings import Finding
 from torchdq.functional import regressor
 from torchdq.learning.evaluation.blocks import MotionRows
+from torchdq.learning.evaluation.diagnostics import QUARTERS, first_of_equals, sign_finding, zero_finding
 from torchdq.learning.identification.augmented import SURE, AugmentedFit, AugmentedSolution
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.logs.checks import CLOCK
@@ -25,7 +27,7 @@ LEFT = 0.4  # most of the squared residual that a fault may leave, to be named; 
 TRIED = 0.7  # the same after one linear step, to be searched further
 LEAST = 1e-4  # part of the torques' variance that a fit must leave for a fault to be looked for
 STEP = 1e-3  # of differences, in the units of the unknowns
-FARTHEST = 0.8  # most offset of a zero, and most tilt [rad or m]
+FARTHEST = 0.8  # most tilt, and twice the most change of a zero at a time [rad or m]
 FACTOR = 3.0  # most factor of a torque, or of times
 PARTS = 20  # parts of the rows, at whose ends a payload may change
 
@@ -42,7 +44,7 @@ class _Fault(NamedTuple):
     most: float
     added: bool = False  # whether its torques do not depend on the fit
     step: float = FARTHEST / 2  # most change of an unknown at a time
-    start: float = 0.0  # of the unknowns
+    start: float | None = None  # of the unknowns, if they are not near zero
 
 
 def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
@@ -58,7 +60,7 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
     besides = torch.cat([offsets, torch.diag_embed(some.qdd.cpu()), body], -1)  # rotors and payloads are no fault
     Z, tau = fit.linear(lambda y: fit.torques(y, some.q, some.qd, some.qdd, evidence.own[fit.rows]))
     plain = fit.solve(Z, measured - tau, besides, rounds=3)
-    settled = fit.solve(Z, measured - tau, besides, rounds=1, left=plain.left)
+    further, settled = (fit.solve(Z, measured - tau, besides, rounds=k, left=plain.left) for k in (1, 7))
 
     def left(found: AugmentedSolution) -> float:
         return float((found.left.square().mean(0) / size)[moved].sum())
@@ -67,17 +69,17 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
         units = STEP * torch.eye(fault.unknowns).double()
         changes = [fault.torques(x + unit, last.y) - fault.torques(x - unit, last.y) for unit in units]
         columns = torch.stack(changes, -1) / (2 * STEP)
-        if last is plain and not fault.start:
-            return settled.with_more(columns)
+        if last is plain and fault.start is None:
+            return further.with_more(columns)
         of_x, at_zero = (Z, fault.torques(x, 0 * last.y)) if fault.added else fit.linear(partial(fault.torques, x))
         return fit.solve(of_x, measured - at_zero, torch.cat([besides, columns], -1), rounds=1, left=last.left)
 
-    before = left(plain)
+    before = min(left(plain), left(settled))  # weights that settle may give up joints that a fault explains
     if before < LEAST * int(moved.sum()):
         return []
-    best, findings = LEFT * before, list[Finding]()
+    named = list[tuple[float, Finding]]()
     for fault in (*_faults(fit, some, _affine(Z, tau)), *_over_time(fit, some, _affine(Z, tau), body)):
-        x = torch.full((fault.unknowns,), fault.start).double()
+        x = torch.full((fault.unknowns,), fault.start or 0.0).double()
         found = step(fault, x, plain)
         if not left(found) < TRIED * before:
             continue
@@ -89,11 +91,12 @@ def fault_findings(evidence: Evidence, estimated: Tensor) -> list[Finding]:
             found = step(fault, x, found)
             if float(change.abs().max()) < 1e-3:
                 break
-        sure = bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
         one = fault.finding(x)
-        if left(found) < best and sure and fault.least < (one.value or 0.0) < fault.most:
-            best, findings = left(found), [one]
-    return findings
+        sure = one.value is None or bool((x.abs() > SURE * found.error[-fault.unknowns :]).any())
+        if left(found) < LEFT * before and sure and fault.least < (one.value or 0.0) < fault.most:
+            named.append((left(found), one))
+    smaller = math.sqrt(before / min((some for some, _ in named), default=before))
+    return first_of_equals(named, f"residuals {smaller:.2g} times smaller")
 
 
 def _sized(finding: Finding, size: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Finding]:
@@ -111,25 +114,24 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
     robot, own = fit.evidence.robot, fit.evidence.own[fit.rows]
     q, qd, qdd = rows.q, rows.qd, rows.qdd
     bodies = _affine(*fit.linear(lambda y: fit.torques(y, q, qd, qdd, 0 * own)))
-    for name, joint, unit in zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True):
+    joints = [*zip(robot.joint_names, robot.joint_types, torch.eye(robot.n).double(), strict=True)]
+    for sign, (name, joint, unit) in product((-1.0, 1.0), joints):
 
-        def zero(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
-            return fit.torques(y, q - (x * unit).to(q), qd, qdd, own)
+        def named(x: Tensor, name: str = name, turns: bool = joint.turns, negated: bool = sign < 0) -> Finding:
+            return sign_finding("columns of all signals", name) if negated else zero_finding(name, float(x), turns)
+
+        for start in (0.0,) if sign < 0 else (None, *QUARTERS) if joint.turns else (None,):
+            yield _Fault(_misread(fit, rows, unit, sign), 1, named, -math.inf, math.inf, start=start)
+    for name, _, unit in joints if robot.n > 1 else ():
 
         def factor(x: Tensor, y: Tensor, unit: Tensor = unit) -> Tensor:
             return whole(y) + x * unit * bodies(y)
 
-        found = f"a far better fit with {{:.3g}} {'rad' if joint.turns else 'm'} taken from it"
-        cure, option = (f"correct q in the log, by {way}" for way in ("Layout(zero=...)", "--zero"))
-        fault = Finding("joint.zero", name, "the zero of q must be that of the description", found, cure, option)
-        yield _Fault(zero, 1, _sized(fault, lambda x: x), -FARTHEST, FARTHEST)
-        if robot.n > 1:
-            found = "a far better fit if those of this one are {:.3g} times what they are to be"
-            ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
-            cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
-            claim = "the torques of all joints must be in one unit"
-            fault = Finding("torque.factor", name, claim, found, cure, option)
-            yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
+        found = "with those of this one divided by {:.3g}"
+        ways = ("Model(gains=True) estimates them", "--estimate-gains estimates them")
+        cure, option = (f"check its torque constant and gear ratio; {way}" for way in ways)
+        fault = Finding("torque.factor", name, "the torques of all joints should be in one unit", found, cure, option)
+        yield _Fault(factor, 1, _sized(fault, lambda x: 1 + x), 1 / FACTOR, FACTOR)
     if robot.gravity is not None and bool(robot.gravity.any()):
         gravity = robot.gravity.double().cpu()
 
@@ -138,11 +140,22 @@ def _faults(fit: AugmentedFit, rows: MotionRows, whole: Callable[[Tensor], Tenso
 
         def of_tilt(x: Tensor) -> Finding:
             numbers = ", ".join(f"{float(g):.3g}" for g in _tilted(gravity, x))
-            claim, angle = "gravity must have the direction of the description", float(x.norm())
-            found = f"a far better fit with the base tilted by {math.degrees(angle):.2g} degrees"
+            claim, angle = "gravity should have the direction of the description", float(x.norm())
+            found = f"with the base tilted by {math.degrees(angle):.2g} degrees"
             return Finding("base.tilt", "", claim, found, f"robot.replace(gravity=[{numbers}]) has it", value=angle)
 
         yield _Fault(tilt, 2, of_tilt, -FARTHEST, FARTHEST)
+
+
+def _misread(fit: AugmentedFit, rows: MotionRows, unit: Tensor, sign: float) -> Torques:
+    """Torques of a fit where a joint [n] has another zero, and this sign in all signals."""
+    s, own = torch.where(unit > 0, sign, 1.0).to(rows.q), fit.evidence.own[fit.rows]
+
+    def torques(x: Tensor, y: Tensor) -> Tensor:
+        q = s * rows.q - (x * unit).to(rows.q)
+        return s.cpu() * fit.torques(y, q, s * rows.qd, s * rows.qdd, s[:, None] * own)
+
+    return torques
 
 
 def _held(robot: Robot, rows: MotionRows) -> Tensor:
@@ -162,9 +175,9 @@ def _over_time(
         s = float(1 + x)
         return fit.torques(y, rows.q, s * rows.qd, s * s * rows.qdd, own)
 
-    found = "a far better fit with steps {:.3g} times as long"
-    finding = _sized(Finding("time.scale", "", "times must be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
-    for start in (0.0, 1.0, -0.5):
+    found = "with steps {:.3g} times as long"
+    finding = _sized(Finding("time.scale", "", "times should be in seconds", found, *CLOCK), lambda x: 1 / (1 + x))
+    for start in (None, 1.0, -0.5):
         yield _Fault(steps, 1, finding, 1 / FACTOR, FACTOR, start=start)
     for k in range(1, PARTS):
         after = body * (torch.arange(len(body)) >= len(body) * k // PARTS)[:, None, None]
@@ -172,8 +185,8 @@ def _over_time(
         def held(x: Tensor, y: Tensor, after: Tensor = after) -> Tensor:
             return whole(y) + after @ x
 
-        claim, cure = "what the arm holds must stay the same", "use the rows before that, or after it, alone"
-        found = f"a far better fit with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
+        claim, cure = "what the arm holds should stay the same", "use the rows before that, or after it, alone"
+        found = f"with {{:.3g}} kg more at its end after {k / PARTS:.0%} of the rows"
         fault = Finding("payload.changed", "", claim, found, cure)
         yield _Fault(held, 4, _sized(fault, lambda x: x[0]), -math.inf, math.inf, added=True, step=math.inf)
 

@@ -90,7 +90,7 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
 
 def negative_gains(robot: Robot, gains: Gains) -> list[Finding]:
     """Findings about gains that are clearly negative."""
-    claim, cure = "the gain of a drive must be positive", "its efforts are counted against the joint's direction"
+    claim, cure = "the gain of a drive should be positive", "its efforts are counted against the joint's direction"
     finding = Finding("gain.negative", "", claim, "{:.3g} +- {:.2g}", cure)
     return of_joints(robot.joint_names, gains.value < -3 * gains.error, finding, gains.value, gains.error)
 

@@ -14,7 +14,6 @@ from torch import Tensor
 from torchdq import effects
 from torchdq.base.checks import tensor_of
 from torchdq.base.tables import summary, table
-from torchdq.dynamics.friction import COLUMNS, STATED
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.effects.steady import at_speeds
@@ -33,6 +32,10 @@ from torchdq.robot import Robot
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
 FORCE = "N m or N"
 PARAMETERS = ("parameter", "estimate", "standard error", "unit", "identifiable")  # heads of tables
+FRICTION = ("joint", "at rest", "at 0.1", "at the fastest", "fastest [rad/s or m/s]")
+STATED = "friction at rest, at 0.1 rad/s or m/s, and at the fastest recorded speed [N m or N]"
+NUMBERED = "numbers in names are speeds [rad/s or m/s], after lugre deflections [rad or m]"
+BASE = ("base parameter", "estimate", "standard error", "unit of the first")
 GAINS = ("joint", "torque per unit of effort", "standard error", "identifiable")
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
@@ -135,13 +138,24 @@ class Identified(NamedTuple):
 
     @property
     def base_names(self) -> tuple[str, ...]:
-        """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
+        """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms; `base_table` has all."""
         return base_names(self.base, self.names, self.errors)
 
     @property
     def base_errors(self) -> Tensor:
         """Standard errors of the base parameters [rank]."""
         return (self.base @ self.spread).norm(dim=1)
+
+    def base_rows(self) -> list[tuple[str, float, float, str]]:
+        """Base parameters, sums of all their terms, with values, standard errors and the units of their first terms."""
+        units = [self.units[int((row == 1).int().argmax())] for row in self.base]
+        values, errors = (self.base @ self.parameters).tolist(), self.base_errors.tolist()
+        return list(zip(base_names(self.base, self.names, self.errors, None), values, errors, units, strict=True))
+
+    @property
+    def base_table(self) -> str:
+        """Table of the base parameters."""
+        return table(BASE, [(name, f"{x:.4g}", f"{e:.2g}", unit) for name, x, e, unit in self.base_rows()])
 
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
@@ -218,20 +232,28 @@ class Identified(NamedTuple):
         if self.gains is not None:
             residuals += f"\n\n{table(GAINS, self.gain_rows())}\n{RESTS}"
         selection = "" if self.selection is None else f"\n\n{self.selection}"
-        friction = "".join(f"\n\n{STATED}:\n{table(COLUMNS, rows)}" for rows in [self.friction_rows()] if rows)
+        rows = self.friction_rows()
+        friction = f"\n{NUMBERED}\n\n{STATED}:\n{table(FRICTION, rows)}" if rows else ""
         return f"{title}\n\n{parameters}{friction}\n\n{residuals}{selection}"
 
     def friction_rows(self) -> list[tuple[str, ...]]:
         """Joints with the friction found at a few speeds, of all terms together; [] if there is none."""
-        found = at_speeds([effect.resolved(self.robot) for effect in self.friction()], self.robot.n)
-        return list(zip(self.robot.joint_names, *found, strict=True)) if found else []
+        fastest, effects = self.fastest.tolist(), [effect.resolved(self.robot) for effect in self.friction()]
+        found = at_speeds(effects, self.robot.n, (0.0, 0.1, fastest))
+        speeds = [f"{x:.3g}" for x in fastest]
+        return list(zip(self.robot.joint_names, *found, speeds, strict=True)) if found else []
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters [k]."""
+        slides = [not joint.turns for joint in self.robot.joint_types]
+        return (*UNITS * len(self.robot.link_names), *(term.units[joint] for term in self.terms for joint in slides))
 
     def parameter_rows(self) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
         """Rows of a table of the parameters of bodies, and of those of joints that are there."""
-        slides, bodies = [not joint.turns for joint in self.robot.joint_types], 10 * len(self.robot.link_names)
-        units = [*UNITS * len(self.robot.link_names), *(term.units[joint] for term in self.terms for joint in slides)]
+        bodies = 10 * len(self.robot.link_names)
         found = (x.tolist() for x in (self.parameters, self.errors, self.identifiable))
-        numbers = zip(self.names, units, *found, strict=True)
+        numbers = zip(self.names, self.units, *found, strict=True)
         rows: list[tuple[str, ...]] = [
             (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if known else "no") for name, unit, x, e, known in numbers
         ]

@@ -257,7 +257,7 @@ def _solvable(signals: Mapping[str, Tensor]) -> Iterator[None]:
 def _still_joints(robot: Robot, qd: Tensor, sign_width: float) -> list[Finding]:
     """Findings about joints that never move faster than `sign_width` in the samples."""
     fastest = qd.abs().amax(0)
-    claim = f"a joint must move faster than sign_width = {sign_width} to be identified"
+    claim = f"a joint should move faster than sign_width = {sign_width} to be identified"
     cure = "its friction and rotor inertia, and all that only its motion shows, are not identifiable"
     units = ["rad/s" if joint.turns else "m/s" for joint in robot.joint_types]
     finding = Finding("joint.unexcited", "", claim, "{:.2g} {}", cure)
@@ -272,7 +272,7 @@ def _notes(problem: _Problem, found: Identified) -> list[Finding]:
         cure = "the model was chosen on parts of it; in motions unlike it errors may be far larger than stated"
         notes.append(Finding("motion.single", "", claim, "one motion", cure, severity="note"))
     ratios = found.robot.mass / robot.mass
-    claim, cure = "the mass found must be near that described", "is it the robot of this description, without a load?"
+    claim, cure = "the mass found should be near that described", "is it the robot of this description, without a load?"
     far = (ratios <= 1 / FAR) | (ratios >= FAR)
     finding = Finding("mass.far", "", claim, "{:.2g} times it", cure, severity="note")
     return notes + of_joints(robot.link_names, far, finding, ratios)
@@ -284,7 +284,7 @@ def _misfits(problem: _Problem, found: Solution, model: Model, explained: bool) 
     # what was tried on blocks that were left out is not asked for
     robot, rows, sign_width, tried = evidence.robot, evidence.recording, evidence.sign_width, problem.selection
     if not found.settled:
-        claim = f"the least squares must settle within {ITERATIONS} iterations"
+        claim = f"the least squares should settle within {ITERATIONS} iterations"
         misfits.append(Finding("fit.unsettled", "", claim, "", "give a stronger prior"))
     if not explained:  # by the description: then no model explains them
         return misfits

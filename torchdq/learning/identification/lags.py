@@ -53,7 +53,7 @@ def _finding(lag: _Lag, step: float, named: bool) -> Finding:
     """Finding about a lag of rows with a step [s], in motions that have names or not."""
     seconds, least = step * lag.rows, "about" if lag.settled else "at least"
     size = f"{1e3 * abs(seconds):.1f} +- {1e3 * step * lag.error:.1f} ms"
-    claim = "torques must not lag the motion, or friction is biased beyond its errors"
+    claim = "torques should not lag behind the motion, which biases friction beyond its errors"
     found = f"torques {least} {size} {'after' if seconds > 0 else 'before'} the motion"
     cause = "were they filtered, stamped by another clock, or late by friction that remembers (effects.LuGre)?"
     cure = f"smooth(log, delay={seconds:.2g}) removes it; {cause}"

@@ -111,7 +111,9 @@ def minimum(
         return e, True
     w, weight = torch.zeros_like(w_0), e.amax(-1).clamp_min(prior)
     if start is not None:
-        w, weight = (V.mT @ start[..., None])[..., 0], torch.full_like(weight, prior)
+        by = (V.mT @ start[..., None])[..., 0]
+        exists = near.distance((V @ by[..., None])[..., 0]).isfinite()  # rounding may take it beyond
+        w, weight = by.where(exists[..., None], 0.0), torch.where(exists, prior, weight)
 
     def parts(w: Tensor) -> tuple[Tensor, Tensor]:
         return (e * (w - w_0).square()).sum(-1), near.distance((V @ w[..., None])[..., 0])

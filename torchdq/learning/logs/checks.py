@@ -34,6 +34,8 @@ CLOCK = (  # cures, in Python's words and in options
 )
 PARTS = 3  # most parts of a log that are named
 AROUND = "read the rows before it or after it, by "
+SECONDS = "write stamps in seconds or, if rows are at an even rate, leave them out by "
+STAMPS = f"{SECONDS}Layout(rate=...)", f"{SECONDS}--rate"
 ELSEWHERE = f"{AROUND}rows=(first, last)", f"{AROUND}--rows FIRST LAST"  # for Python, and for the command line
 TOO_FAR = (
     "are these degrees, or millimetres of a joint that slides? {} reads degrees; are these motors before their gears? "
@@ -56,12 +58,8 @@ def require_numbers(table: Signals) -> None:
         raise LogError(fault, where=table.path)
     values = np.column_stack([table.time, *table.blocks.values()])
     for row, column in np.argwhere(~np.isfinite(values))[:1]:
-        cure = ELSEWHERE
-        if row == 0 and np.isnan(values[0]).all():
-            words = "a row of words or units must be removed, or left out by"
-            python, option = rows_option(table.before + 1, "last")
-            cure = f"{words} {python}", f"{words} {option}"
-        claim = f"{table.cell(row, column)} is not a finite number"
+        cell = str(table.cell(row, column))
+        cure, claim = STAMPS if cell.count(":") == 2 else ELSEWHERE, f"{cell} is not a finite number"
         name = [name for names in table.names.values() for name in names][column]
         table.refuse(row, name, Finding("cell.number", "", claim, "", *cure))
 
@@ -166,7 +164,7 @@ def clock_findings(table: Signals) -> list[Finding]:
         return []
     factor = float(ratios.mean())
     found = f"positions that change {factor:.3g} times as much as velocities say"
-    return [Finding("time.scale", "time", "times must be in seconds", found, *CLOCK, value=factor)]
+    return [Finding("time.scale", "time", "times should be in seconds", found, *CLOCK, value=factor)]
 
 
 def _rates(table: Signals, signal: str, rate: str) -> tuple[np.ndarray, np.ndarray]:

@@ -43,9 +43,9 @@ class LogWarning(_AboutLog, UserWarning):
     Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
 
     >>> from torchdq.findings import Finding
-    >>> claim = "the sign of tau must be that of the description"
+    >>> claim = "the sign of tau should be that of the description"
     >>> print(LogWarning(Finding("torque.sign", "elbow", claim)))
-    elbow: the sign of tau must be that of the description
+    elbow: the sign of tau should be that of the description
     """
 
     __module__ = "torchdq.learning"

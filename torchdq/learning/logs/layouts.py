@@ -32,7 +32,7 @@ class Layout:
             of a joint whose number is None.
         cutoff_qd, cutoff_tau: frequencies of the low-pass filters of velocities and torques [Hz], for `smooth`; None:
             8 Hz, or a quarter of the rate of the rows where that is less.
-        farthest: position beyond which a column is refused as one in degrees or millimetres [rad or m].
+        farthest: position beyond which a column is taken to be in degrees or millimetres, and refused [rad or m].
         fastest: speed beyond which it is refused [rad/s or m/s].
         columns: names of "time", "q", "qd", "tau" (the effort), "qdd" [rad/s^2 or m/s^2] and "command" (what the drives
             were asked for, kept as it is), where they are not time, q1, q2 ..., qd1 ..., tau1 ...: a pattern, in which

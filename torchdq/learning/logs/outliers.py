@@ -48,7 +48,7 @@ def outlier_findings(names: Sequence[str], x: np.ndarray, first: int = 0) -> lis
         more = f" and {len(rows) - SHOWN} more rows" if len(rows) > SHOWN else ""
         size = f"{some}{more}, elsewhere up to {np.quantile(abs(x[:, j]), 1 - OUTER):.2g}"
         cure = "least squares follow a few such rows more than all the others; delete these rows from the log"
-        claim = "tau must not leap in single rows"
+        claim = "tau should not leap in single rows"
         findings.append(Finding("torque.outliers", names[j], claim, size, cure, value=len(rows)))
     return findings
 
@@ -63,7 +63,7 @@ def clipped_findings(names: Sequence[str], x: np.ndarray) -> list[Finding]:
             rest = y[y < most]
             share, next = float((y == most).mean()), float((rest == rest.max(initial=-np.inf)).sum() / len(y))
             if most and len(rest) and share > OFTEN and share > CROWDED * next:
-                claim = "torques must not be cut off"
+                claim = "torques should not be cut off"
                 found = f"{share:.1%} of the rows at {sign * most:.3g}, the {word} value"
                 cure = "raise the limit of the drive or of the recording, or move more slowly"
                 findings.append(Finding("torque.clipped", name, claim, found, cure, value=share))
@@ -88,7 +88,7 @@ def frozen_findings(names: Sequence[str], x: np.ndarray, q: np.ndarray, time: np
         if time[end] - time[start] < FROZEN or usual > 0.5 or len(equal) * usual ** (end - start - 1) > CHANCE:
             continue
         if (np.ptp(q[start : end + 1, joints], axis=0) > np.maximum(travel[joints], 1e-3)).any():
-            claim, of = "it must change while the joint moves", ", ".join(names[j] for j in joints)
+            claim, of = "it should change while the joint moves", ", ".join(names[j] for j in joints)
             seconds = float(time[end] - time[start])
             found = f"the same value for {seconds:.2g} s from row {first + start} on"
             cure = "leave these rows out, or the log"

@@ -8,10 +8,10 @@ import csv
 import gzip
 import io
 import math
-import re
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +28,7 @@ MARKS = {  # that a text in another encoding than UTF-8 starts with; the longer 
     "utf-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
 }
 SEPARATORS = ";\t,|"  # of the columns of a text, the first that its rows hold; without any: blanks
+COMMENTS, DEEPEST = ("#", "%"), 1000  # what they begin with; lines among which the first numbers are
 DECIMAL_COMMAS = ";\t"  # separators besides which a comma is that of a number
 
 Rows = tuple[int, int] | None  # first row and the one after the last; None: all
@@ -59,15 +60,16 @@ def rows_option(first: object, last: object) -> tuple[str, str]:
 
 
 def text_table(path: Path, content: bytes, rows: Rows) -> Table:
-    """Table in a text: numbers between commas, semicolons, tabs, bars or blanks, below a line of names or not."""
+    """Table in a text: numbers between commas, semicolons, tabs, bars or blanks, below a line of names or not.
+
+    Lines above the names are left out, and lines of words, such as units, between the names and the numbers.
+    """
     lines = _decoded(path, content).rstrip().splitlines()
     if not lines:
         raise LogError(Finding("log.empty", "", "it is empty"), where=path)
-    top = 0  # lines of comments, of which the last may hold the names
-    while lines[top].startswith(("#", "%")) and top + 1 < len(lines) and not _numbers(lines[top + 1]):
-        top += 1
+    top, numbers = _head(lines)
     head = lines[top]
-    row = next((line for line in lines[top + 1 :] if line.strip()), head)
+    row = next((line for line in lines[max(numbers, top + 1) :] if line.strip()), head)
     seen = (row, "" if " " in row else head)
     separator = next((x for text in seen for x in SEPARATORS if x in text), None)
     words = next(csv.reader([head], delimiter=separator)) if separator else head.strip("#% ").split()
@@ -77,6 +79,8 @@ def text_table(path: Path, content: bytes, rows: Rows) -> Table:
     heads = [bare(word) for word in words] if header else [str(k + 1) for k in range(width)]
     before, end = rows or (0, None)
     top += header or said
+    while top < numbers and not any(map(is_numeric, _cells(lines[top]))):
+        top += 1
     body, first = lines[top:][before:end], top + before + 1
     if separator and separator in DECIMAL_COMMAS:
         body = [line.replace(",", ".") for line in body]
@@ -99,16 +103,36 @@ def text_table(path: Path, content: bytes, rows: Rows) -> Table:
     return Table(path, heads, read, lambda i, k: repr(body[i].split(separator)[k]), first, before)
 
 
-def _numbers(line: str) -> bool:
-    """Whether a line holds numbers alone."""
-    return all(is_numeric(cell.strip(' "')) for cell in re.split("[;\\t,|]| +", line.strip()))
+def _head(lines: list[str]) -> tuple[int, int]:
+    """Lines of the names, which is the first one of numbers where there are none, and of the first numbers."""
+    cells = [_cells(line) for line in lines[:DEEPEST]]
+    numeric = [2 * sum(map(is_numeric, row)) > len(row) for row in cells]
+    alike = (len(row) == len(after) for row, after in pairwise(cells))
+    numbers = next((i for i, (yes, also) in enumerate(zip(numeric[:-1], alike, strict=True)) if yes and also), 0)
+    top = numbers
+    while top and len(cells[top - 1]) == len(cells[numbers]) and not lines[top].startswith(COMMENTS):
+        top -= 1
+    return (top - 1 if 0 < top == numbers and not lines[top - 1].startswith(COMMENTS) else top), numbers
+
+
+def _cells(line: str) -> list[str]:
+    """Cells of a line, whose numbers have decimal points."""
+    separator = next((x for x in SEPARATORS if x in line), None)
+    line = line.replace(",", ".") if separator and separator in DECIMAL_COMMAS else line
+    return [cell.strip(' "') for cell in line.strip("#% ").split(separator)]
 
 
 def _decoded(path: Path, content: bytes) -> str:
-    """Text in UTF-8, or in the encoding that its first bytes name; unpacked if gzip has packed it."""
+    """Text in UTF-8, in the encoding that its first bytes name, or in that of Windows; unpacked if gzip packed it."""
     try:
         content = gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
-        return content.decode(next((name for name, marks in MARKS.items() if content.startswith(marks)), "utf-8-sig"))
+        marked = next((name for name, marks in MARKS.items() if content.startswith(marks)), None)
+        try:
+            return content.decode(marked or "utf-8-sig")
+        except UnicodeDecodeError:
+            if marked or b"\0" in content:
+                raise
+            return content.decode("cp1252")
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as fault:
         claim = f"damaged or not a text ({fault})"
         raise LogError(Finding("log.damaged", "", claim, "", "save it as UTF-8 text"), where=path) from fault
