@@ -67,8 +67,8 @@ class RobotVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of environments.
-        task: "reach", "track", "walk" or "wipe", an object like those of `torchdq.envs.tasks`, or a
-            `torchdq.envs.TorchTask`.
+        task: "reach", "track", "walk", "wipe", "push", "lift" or "pick", an object like those of
+            `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot, with a fixed or a floating base; to reach, it
             needs an end effector. Its loops are closed at every start. None: a Panda, or a Go2 to walk.
         effects: effects of the scene; None: those of the task, or `torchdq.scene.defaults.default_effects(robot)`.

@@ -60,15 +60,18 @@ WEIGHTS = {
 class Walk(EpisodeTask):
     """Follow a commanded velocity of the base on feet, from a stand.
 
-    Goal: forward and sideways velocity [m/s] and yaw rate [rad/s] of the base. Actions: offsets of the targets of the
-    servos from the stand, full ones 0.9 / `stiffness` = 1.5 rad. Observation, in the order and with the factors of
-    `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the direction of
-    gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last action. Reward:
-    the sum of the terms in `WEIGHTS`, which `info` has one by one, times the step, and at least zero. The episode ends
-    where the base tilts by more than 53 degrees or sinks below `lowest`, or where any other contact point touches.
+    Goal: forward and sideways velocity [m/s] and yaw rate [rad/s] of the base, drawn for every episode: 0.4 to 1.1
+    m/s ahead, nothing sideways, and -1 to 1 rad/s. An action displaces the targets of the servos from the stand. A full
+    one is 0.9 / `stiffness` = 1.5 rad, so that softer servos reach as much torque. Observation, in the order and with
+    the factors of `SEEN`: velocity of the base and of the goal, angular velocity and yaw rate of the goal, and the
+    direction of gravity, in axes of the base; offsets of the joints from the stand, their velocities, and the last
+    action. Reward: the sum of the terms that `info` lists, weights included, times the step; a negative sum counts as
+    zero. The argument `weights` replaces weights. End of an episode: the base tilts by more than 53 degrees or sinks
+    below `lowest`, or a `fatal` point touches the ground.
 
     By default the ground's friction is 0.24 to 1.2 and its stiffness differs by a factor of ten, masses differ by up
-    to 10 %, and the base is pushed.
+    to 10 %, and every 3 to 8 s the base is pushed for 0.1 s by up to 0.3 of the weight along x and y. Only the feet
+    touch the ground: knees and trunk pass through it unless `fatal` names their points.
 
     Args:
         forward, sideways: least and largest commanded velocity [m/s].

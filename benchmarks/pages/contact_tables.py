@@ -107,7 +107,9 @@ SECTIONS = {  # of the page of an effect: title, text and tables
             "Impacts are first-order accurate, and become plastic in long steps: take 1 to 2 ms for jumps and bounces, "
             "5 ms for walking, 10 ms for standing and wiping. The friction impulse of impacts and the energy of falls "
             "are right at every step size and stiffness. Expected values are analytical, except for the jump height "
-            "and the friction impulse of MuJoCo, with steps of 0.2 ms and 2 ms.",
+            "and the friction impulse of MuJoCo, with steps of 0.2 ms and 2 ms. The jump is that of servos with 120 "
+            "N m/rad and no torque limits; its height is that of the base above the ground. [A robot with "
+            "feet](../guides/legs.md#which-step) has the height gained in a jump within the limits.",
             ("accuracy", "standing"),
         ),
         "Stability": (

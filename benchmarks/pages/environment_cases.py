@@ -373,7 +373,14 @@ ENVIRONMENTS: dict[str, Environment] = {
         "go2",
         "gravity, rotors, servos, contact of the feet, and a push on the base",
         (),
-        "if the base tilts by more than 53 degrees or sinks below half its height, or the simulation failed",
+        "if the base tilts by more than 53 degrees or sinks below half its height, another contact point touches (by "
+        "default there is none), or the simulation failed",
+        about=(
+            "[A robot with feet](../guides/legs.md#learn-to-walk) learns it, and tests the policy in MuJoCo.",
+            "The observation has the linear velocity of the base, which no sensor of a real Go2 measures: on hardware "
+            "it comes from a state estimator. "
+            '`TorchTask("walk", observation=..., bounds=...)` is the task with another observation.',
+        ),
     ),
     "wipe": Environment(
         Wipe,

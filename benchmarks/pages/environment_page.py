@@ -22,7 +22,7 @@ from pages.formulas import tex
 from pages.pictures import Curve, Picture, svg
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.effects import Contact
-from torchdq.envs import RobotVectorEnv, episode
+from torchdq.envs import Pushes, RobotVectorEnv, episode
 from torchdq.envs.actions import Kind
 from torchdq.envs.render import Painter
 from torchdq.envs.task_names import task_of
@@ -105,8 +105,8 @@ def page(task: str) -> str:
         *[f"$$\n{tex(formula, frozenset({'action'}))}\n$$" for formula in said.formulas],
         *_paragraphs(case.task, "Reward: ", "Here "),
         *([] if case.reward is None else [case.reward.words]),
-        "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
-        f"reward {episode.WORST:g}.",
+        "It is computed from the true state, not from measurements. If the simulation fails, because a state is not "
+        f"finite, the reward of that step is {episode.WORST:g} instead.",
         "## End of an episode",
         table(
             ("flag", "condition"),
@@ -118,10 +118,10 @@ def page(task: str) -> str:
         "## Start of an episode",
         f"{start.summary} An episode starts from {case.task().draws(robot)} random numbers, determined by the seed: "
         "row i of a batch with the seed s is bitwise the same as the single environment with the seed s + i. "
-        "[`randomise`](index.md#domain-randomisation) draws parameters of the robot as well.",
+        "[`randomise`](index.md#domain-randomisation) draws parameters of the robot and of effects.",
         "## Effects",
         f"With `effects=None` {case.effects}. For `{robot.name}`:",
-        table(("effect", "parameters"), [_effect(effect) for effect in envs.scene.effects]),
+        table(("effect", "parameters"), _effects(task, robot)),
         f"One step is {dt:g} s, in {envs.scene.substeps} substeps of `{type(envs.scene.integrator).__name__}`.",
         "## info",
         table(("entry", "meaning"), [(f"`{name}`", words) for name, words in case.info.items()]),
@@ -142,7 +142,7 @@ def _paragraphs(task: type, *about: str) -> list[str]:
     sentences = [
         words
         for paragraph in documented(task, frozenset({"action"})).text
-        for words in re.split(r"(?<=\.)\s+(?=Goal|Observation|Success|Reward|Reference)", paragraph)
+        for words in re.split(r"(?<=\.)\s+(?=Goal|Observation|Success|Reward|Reference|End)", paragraph)
     ]
     return [sentence(x) for x in sentences if x.startswith(about)]
 
@@ -190,17 +190,30 @@ def _actions(task: str, robot: Robot) -> str:
     return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
 
 
-def _effect(effect: Any) -> tuple[str, str]:
+def _effects(task: str, robot: Robot) -> list[tuple[str, str]]:
+    """Rows of the table of effects, with the ranges of what is drawn, of many episodes."""
+    envs = RobotVectorEnv(1024, task, robot)
+    envs.reset(seed=0)
+    pushes = envs.task.defaults(robot).get("pushes", {})
+    return [_effect(effect, pushes.get(getattr(effect, "name", None))) for effect in envs.scene.effects]
+
+
+def _effect(effect: Any, pushes: Pushes | None) -> tuple[str, str]:
     name = type(effect).__name__
     numbers = [f"{k} {_numbers(getattr(effect, k))}" for k in effect.SHAPES if k not in ("warming",)]
     numbers = [x for x in [effect.label().partition(": ")[2]] if x] + numbers
+    if pushes:
+        wrench, (least, most) = ", ".join(f"{x:.3g}" for x in pushes.wrench), pushes.every
+        numbers = [f"up to {wrench} [N, N m] along each axis for {pushes.duration:g} s, every {least:g} to {most:g} s"]
     return f"[{name}](../effects/{effect_address(name)})", "; ".join(numbers)
 
 
 def _numbers(x: Any) -> str:
-    """Numbers of all joints, once if they are equal."""
+    """Numbers of all joints, once if they are equal, or the range of those that are drawn."""
     if isinstance(x, torch.Tensor):
-        return "drawn"
+        low, high = float(x.min()), float(x.max())
+        digits = 2 if high > 1.5 * low else 3
+        return f"drawn, {low:.{digits}g} to {high:.{digits}g}"
     row = x if isinstance(x, tuple) else (x,)
     return f"{row[0]:.4g}" if len(set(row)) == 1 else ", ".join(f"{value:.4g}" for value in row)
 

@@ -9,6 +9,7 @@ WEIGHTS = {
     "CHANGELOG.md": 0,
     "contributing.md": 0.2,
     "hard-cases.md": 0.3,
+    "glossary.md": 0.5,
     "paper.md": 0.5,
     "prices.md": 0.5,
     "troubleshooting.md": 2,

@@ -157,6 +157,11 @@ SEARCHED = {  # what people type, and the page that answers it
     "URDF not loading": "troubleshooting.html#urdf-not-loading",
     "slow": "troubleshooting.html",
     "nan": "troubleshooting.html#nan-in-a-simulation",
+    "hand guiding": "guides/controller.html#gravity-compensation-and-hand-guiding-in-c",
+    "ros2_control": "guides/controller.html",
+    "brax": "guides/million.html#coming-from-isaac-lab-mjx-or-brax",
+    "terrain": "guides/legs.html#slopes-waves-maps",
+    "humanoid": "guides/legs.html#humanoids-and-other-robots-with-fewer-than-four-feet",
 }
 
 

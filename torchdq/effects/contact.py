@@ -1,4 +1,4 @@
-"""Contact of points and spheres with the ground and with objects, implicit in the step, with friction that sticks.
+"""Contact of points and spheres with the ground and with objects, implicit in the step, with Coulomb friction.
 
 A step h takes the normal force of Hunt and Crossley and the friction of bristles at its end, where the point has the
 velocity u' (depth d, normal n, bristles z, coefficients as at the start):
@@ -134,7 +134,7 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Contact(BodyEffect):
-    """Compliant contact of points of the robot, or of objects, with the ground or objects, with friction that sticks.
+    """Compliant contact with Coulomb friction, of points of the robot or of objects with the ground or objects.
 
         f_n = k d (1 + c dd) >= 0,   |f_t| <= mu f_n
 
