@@ -144,7 +144,7 @@ VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), effects.Viscous(), "coefficien
 COULOMB = Term("coulomb", FORCE, effects.Coulomb(), "coulomb", "friction", dry=True)
 OFFSET = Term("offset", FORCE, signed=True)
 
-SPEEDS, WIDTHS = (0.1, 0.3, 1.0), (0.03, 0.3, 1.0)  # of Stribeck and of saturating friction [rad/s or m/s]
+SPEEDS, WIDTHS = (0.1, 0.3), (0.03, 0.3, 1.0)  # of Stribeck and of saturating friction [rad/s or m/s]
 BRISTLES = (5e-4, 2e-3, 1e-2)  # [rad or m]
 SHAPES = (  # friction of other shapes, each of which lowers the errors on recordings of real arms
     Term("load", ("1", "1"), effects.LoadDependent(), "coefficient", dry=True, loaded=True),
