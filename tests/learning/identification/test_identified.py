@@ -36,6 +36,8 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     assert float(found.coefficients("load").min()) > 0.3
     with warned(UserWarning):
         file = torchdq.Robot.from_urdf(found.to_urdf(PAIR))
+        alone = torchdq.Robot.from_urdf(found.to_urdf())
+    assert torch.allclose(alone.mass, file.mass, rtol=1e-12) and torch.allclose(alone.damping, file.damping)
     rigid = torchdq.inverse_dynamics(found.robot, q, qd, qdd)
     whole, signs = found.predict(q, qd, qdd).tau - rigid, sign(qd)
     for j in range(2):

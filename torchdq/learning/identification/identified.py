@@ -200,7 +200,7 @@ class Identified(NamedTuple):
         damping, friction = self.simple.to(self.robot.damping)
         return self.robot.replace(damping=damping, friction=friction)
 
-    def to_urdf(self, original: Any) -> str:
+    def to_urdf(self, original: Any = None) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
         Its viscous and Coulomb friction are those of `with_simple_friction`. A `UserWarning` names friction of other
@@ -208,7 +208,8 @@ class Identified(NamedTuple):
         from the file are wrong by that.
 
         Args:
-            original: the file that the robot was read from, as in `Robot.from_urdf`.
+            original: the file that the robot was read from, as in `Robot.from_urdf`; None: the text is written from the
+                robot alone.
         """
         none = [term.name for term in (ROTOR, OFFSET) if term in self.terms]
         others = [term.name for term in self.terms if term not in (ROTOR, VISCOUS, COULOMB, OFFSET)]
