@@ -336,5 +336,6 @@ class Passes(NamedTuple):
         what = Stage(problem.scene.spec, "step", problem.objective, policy=policy, unguarded=True)
         repeated = Repeated(problem.steps, tuple(start), tuple(stepped), ("cost",))
         found = evaluate(what, {**start, **stepped, **given}, problem.scene.backend, repeated=repeated)
-        planned = found["planned"].view(torque.shape)  # one number of a task has no axis
+        planned = found["planned"]
+        planned = planned if planned.ndim == torque.ndim else planned[..., None]  # one number of a task has no axis
         return {name: found[name] for name in start}, planned, found["cost"]

@@ -165,11 +165,10 @@ class Receding:
         if last is None:
             found = self._solved(passes, state, start, None)
             return found, torch.where(_known(found)[:, None], found.torque[0], torch.nan)
-        states = {name: _moved(x) for name, x in last.states.items()}
-        last = last._replace(states=states, torque=_moved(last.torque), gain=_moved(last.gain))
+        states, last = joined(last.states)[1:], last._replace(torque=_moved(last.torque), gain=_moved(last.gain))
         last = last._replace(status=torch.full_like(last.status, STOPPED), damping=torch.zeros_like(last.damping))
-        x, u, cost = passes.forward(start, last.torque, last.followed)
-        found = last._replace(states=x, torque=u, cost=cost.nan_to_num(torch.inf, torch.inf))
+        x, u, cost = passes.forward(start, last.torque, (last.gain, states))
+        found = last._replace(states=x, torque=u, cost=cost)
         found = improved(passes, start, found, self.iterations, None, lambda _: None)
         if math.isfinite(found.cost.sum() + found.gain.sum()):
             return found, found.torque[0]
@@ -178,6 +177,7 @@ class Receding:
         if len(new):
             found.put(new, self._solved(passes, state, start, new))
         torque = torch.where(_known(found)[:, None], found.torque[0], torch.nan)
+        last = last._replace(states={name: _moved(x) for name, x in last.states.items()})
         found.put(kept, last.among(kept))  # the next state finds the plan where it would have been
         return found, torque
 
