@@ -1,10 +1,10 @@
-"""What each shape of friction earns on recordings of real arms: errors of `identify` that may not choose it.
+"""Value of each shape of friction on recordings of real arms: errors of `identify` without it.
 
     python benchmarks/friction_shapes.py DATA [--quick] [--json FILE] [--page]
 
 Splits are those of `splits.py`. Where the model that was chosen has a shape at some joint, the motions are identified
 again without it, and others may take its place. The numbers are errors on the motions that took no part, RMSE over
-standard deviation, mean over joints, without the shape over with it: above 1 it earns something.
+standard deviation, mean over joints, without the shape divided by those with it: above 1 the shape lowers the error.
 """
 
 from __future__ import annotations

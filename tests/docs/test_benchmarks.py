@@ -135,7 +135,7 @@ def test_a_diagram_is_that_of_its_script(name):
 
 @pytest.mark.parametrize("name", thinned(terminals.COMMANDS, ("report",)))
 def test_a_terminal_shows_what_the_command_prints(name):
-    """Words and lines; the digits of an identification depend on the processor."""
+    """Compared are words and lines, since digits of an identification differ between processors."""
     kept = (terminals.FOLDER / f"terminal_{name}.svg").read_text("utf-8")
     drawn = terminals.picture(name, terminals.printed(name))
     kept, drawn = ([re.sub(r"\d", "0", x) for x in re.findall(r">([^<\n]+)<", text)] for text in (kept, drawn))

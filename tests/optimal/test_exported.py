@@ -54,13 +54,13 @@ class InC:
         self.memory = torch.full([sum(map(math.prod, axes.values())) + 2 * plan], torch.nan, dtype=torch.float64)
         parts = self.memory.split([*map(math.prod, axes.values()), 2 * plan])
         self.at = {name: x.view(of) for (name, of), x in zip(axes.items(), parts[:-1], strict=True)}
-        self.library, self.name = loaded(made, "-std=c99", "-O0"), made.function
+        self.compiled, self.name = loaded(made, "-std=c99", "-O0"), made.function
         self.called("begin")
 
     def called(self, name, *tensors):
         """Status of a call."""
         pointers = [ctypes.c_void_p(x.data_ptr()) for x in (self.memory, *tensors)]
-        return getattr(self.library, f"{self.name}_{name}")(*pointers)
+        return getattr(self.compiled, f"{self.name}_{name}")(*pointers)
 
     def tick(self, state):
         """Status, torques and gains."""

@@ -182,7 +182,7 @@ class Horizon(NamedTuple):
     ticks: Sequence[Tensor]  # golden vectors [ticks, ...]: states, torques of all steps, gains of the first
     iterations: int  # of a tick
     name: str
-    library: Library
+    mathematics: Library  # source of sine, cosine and roots
 
     @property
     def members(self) -> dict[str, Member]:
@@ -226,7 +226,7 @@ class Horizon(NamedTuple):
         def function(name: str, what: Computation, taken: Sequence[str]) -> CFunction:
             arguments = [Argument(x, math.prod(what.axes(x)), x in of.shared) for x in taken]
             single = self.plan.torque.dtype == torch.float32
-            return CFunction(what.program(tuple(arguments)), f"{self.name}_{name}", single, self.library)
+            return CFunction(what.program(tuple(arguments)), f"{self.name}_{name}", single, self.mathematics)
 
         return function("step", step, along), function("knot", Knot(spec, objective, boxed), [*at, *of.bounds()])
 

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import require_count, require_number, require_object, require_tensor
+from torchdq.base.checks import require_count, require_number, require_object
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
-from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, joined
+from torchdq.optimal.problem import CONVERGED, DIVERGED, STALLED, STOPPED, Passes, Plan, Problem, expanded, joined
 from torchdq.optimal.sampling import Sampling
 from torchdq.program.transforms import outside_of_graphs
 from torchdq.scene.state import State, require_state
@@ -133,7 +133,7 @@ def solve(
     near = torque if isinstance(torque, Plan) else None
     torque = torque.torque if isinstance(torque, Plan) else torque
     with torch.no_grad(), Progress(f"optimal control, {batch.numel()} rows") as notice:
-        u = problem.holding(state) if torque is None else _started("torque", torque, (steps, *state.q.shape))
+        u = problem.holding(state) if torque is None else expanded("torque", torque, (steps, *state.q.shape))
         u, passes = by_rows(u, 1), Passes.of(problem, state.q, inputs)
         start = {name: by_rows(x, 0) for name, x in state.rows().items()}
         if isinstance(method, Sampling):
@@ -146,7 +146,7 @@ def solve(
         x, v, cost = passes.forward(start, u, follow)
         if states is not None:
             own = {
-                name: by_rows(_started(name, y, (steps + 1, *batch, y.shape[-1])), 1)
+                name: by_rows(expanded(name, y, (steps + 1, *batch, y.shape[-1])), 1)
                 for name, y in states.rows().items()
             }
             far = torch.stack([(y - x[name]).abs().amax((0, 2)) for name, y in own.items()]).amax(0)
@@ -155,24 +155,14 @@ def solve(
         return planned(passes, batch, converged(passes, start, found, torque is None, iterations, tolerance, notice))
 
 
-def _started(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Start of a solution, with all batch axes."""
-    require_tensor(name, x)
-    try:
-        return x.expand(shape)
-    except RuntimeError as error:
-        expected = ", ".join(map(str, shape))
-        raise ArgumentError(f"{name} to begin with must have the shape [{expected}], found {tuple(x.shape)}") from error
-
-
 def by_rows(x: Tensor, axis: int) -> Tensor:
     """Tensor whose batch axes, between an axis and the last, are one of rows."""
     return x.detach().flatten(axis, -2) if x.ndim > axis + 1 else x.detach().unsqueeze(axis)
 
 
-def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor | None = None) -> Found:
-    """Rows to be solved of states, torques and their costs; None: infinite, since torques do not lead to the states."""
-    cost = torch.full_like(torque[0, :, 0], torch.inf) if cost is None else cost.nan_to_num(torch.inf, torch.inf)
+def begun(passes: Passes, states: dict[str, Tensor], torque: Tensor, cost: Tensor) -> Found:
+    """Rows to be solved of states, torques and their costs, infinite where they are not finite."""
+    cost = cost.nan_to_num(torch.inf, torch.inf)
     count = torch.zeros_like(cost, dtype=torch.int64)
     gain = torque.new_empty(*torque.shape, passes.size)
     return Found(states, torque, gain, cost, torch.zeros_like(cost), count + STOPPED, count)

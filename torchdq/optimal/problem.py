@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.call import Repeated, evaluate
-from torchdq.base.checks import frozen, require_choice, require_count, require_object, tensor_of
+from torchdq.base.checks import frozen, require_choice, require_count, require_object, require_tensor, tensor_of
 from torchdq.effects.model import Gravity
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
@@ -216,15 +216,16 @@ def joined(rows: Mapping[str, Tensor]) -> Tensor:
     return found[0] if len(found) == 1 else torch.cat(found, -1)
 
 
-def _expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
+def expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
     """Tensor of every row; raises with its name unless its batch axes are those of the states."""
+    require_tensor(name, x)
     try:
         return x.expand(shape)
     except RuntimeError as error:
         expected = ", ".join(map(str, shape))
         raise ArgumentError(
-            f"{name} must expand to the shape [{expected}] for these states, found {tuple(x.shape)}; a problem of many "
-            "goals starts from as many states"
+            f"{name} must expand to the shape [{expected}] for these states, found {tuple(x.shape)}; a batch of problems "
+            "needs as many starts"
         ) from error
 
 
@@ -254,16 +255,16 @@ class Passes(NamedTuple):
             if name in inputs or (name not in scene.parameters and x.ndim > len(batch) + len(axes)):
                 whole = x.reshape(len(x), *(1,) * (len(batch) + 1 - x.ndim + len(axes)), *x.shape[1:])
                 if whole.shape[1:] != (*(1,) * len(batch), *rest):
-                    whole = _expanded(name, whole, (problem.steps, *batch, *rest))
+                    whole = expanded(name, whole, (problem.steps, *batch, *rest))
                 rows = whole.shape[1 : whole.ndim - len(axes)].numel()
                 stepped[name] = whole.reshape(problem.steps, rows, *rest)  # [steps, 1, ...] of all rows
             elif name in scene.parameters and x.ndim == len(axes):
                 shared[name] = x
             else:
-                fixed[name] = _expanded(name, x, (*batch, *rest)).reshape(count, *rest)
+                fixed[name] = expanded(name, x, (*batch, *rest)).reshape(count, *rest)
         limits = problem.limits(like)
         if limits is not None:
-            limits = tuple([_expanded("limits of torques", x, like.shape).reshape(count, -1) for x in limits])  # type: ignore[assignment]
+            limits = tuple([expanded("limits of torques", x, like.shape).reshape(count, -1) for x in limits])  # type: ignore[assignment]
         return cls(problem, stepped, fixed, shared, limits, sum(scene.spec.displaced.values()))
 
     def among(self, rows: Tensor) -> Passes:
