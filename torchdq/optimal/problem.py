@@ -224,8 +224,8 @@ def expanded(name: str, x: Tensor, shape: tuple[int, ...]) -> Tensor:
     except RuntimeError as error:
         expected = ", ".join(map(str, shape))
         raise ArgumentError(
-            f"{name} must expand to the shape [{expected}] for these states, found {tuple(x.shape)}; a batch of problems "
-            "needs as many starts"
+            f"{name} must expand to the shape [{expected}] for these states, found {tuple(x.shape)}; a batch of "
+            "problems needs as many starts"
         ) from error
 
 
